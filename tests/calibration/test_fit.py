@@ -53,6 +53,7 @@ def test_a_difference_below_a_tick_makes_no_fit_worse():
     before = PredictionErrors(*[np.array([0.02, 0.0006])] * 2)
     after = PredictionErrors(*[np.array([0.018, 0.0015])] * 2, resolution=0.001)
     assert not predicts_worse(before, after)
+    assert error_growth(before, after) > 1.5, "what is said of the errors is what they are"
     assert predicts_worse(before, after._replace(resolution=0.0005))
     assert predicts_worse(before, after._replace(position=np.array([0.022, 0.0006])))
 

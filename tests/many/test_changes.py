@@ -184,3 +184,16 @@ def test_the_logs_that_judge_tell_as_much_as_those_that_are_fitted():
     moving = [k % 3 == 0 for k in used.logs]
     assert np.mean(moving[-6:]) > 0.6 < np.mean(moving[:-6])
     assert "27 that tell most" in used.sentence
+
+
+def test_of_long_logs_another_one_judges():
+    rng, nothing = np.random.default_rng(1), None
+    for rows, count in ((9000, 2), (4000, 2), (3000, 4)):
+        t = np.arange(rows) / 50
+        each = [np.cumsum(rng.normal(size=(rows, 1)), axis=0) / 50 for _ in range(7)]
+        records = {k: Record(t, q, np.roll(q, 4, axis=0)) for k, q in enumerate(each)}
+        folder = _Folder([nothing] * 7, nothing, nothing, records, [])  # pyright: ignore[reportArgumentType]
+        used = folder.choose(range(7))
+        assert used.judges == 1
+        assert len(set(used.logs)) == len(used.logs) >= count
+        assert f"{len(used.logs) - 1} are fitted, and 1 judge" in used.sentence

@@ -120,7 +120,8 @@ def survey_log(log: Any) -> LogSurvey:
 def _of_data_set(found: LogSurvey) -> LogSurvey:
     """The survey with what a LeRobot data set says of its robot, if the log is in one: its kind, `so101` for
     `so101_follower`, no columns of a gripper, and the units of positions that the calibration of the arm shows."""
-    folder = next((each for each in Path(part_of(found.log)[0]).parents if (each / INFO).is_file()), None)
+    # Its files are in `data/chunk-000/`; what lies farther above a log is not about it.
+    folder = next((each for each in Path(part_of(found.log)[0]).parents[:3] if (each / INFO).is_file()), None)
     if folder is None or not (info := _json(folder / INFO)):
         return found
     calibration: dict[str, Any] = next(filter(None, (_json(folder / name) for name in _CALIBRATIONS)), {})

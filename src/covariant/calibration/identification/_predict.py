@@ -87,15 +87,18 @@ def needed_substeps(model: MechanicalSystem, rows: Rows) -> int:
     return int(np.clip(np.ceil(needed), 1, MOST_SUBSTEPS))
 
 
-def error_growth(before: PredictionErrors, after: PredictionErrors) -> float:
-    """Ratio of the RMS position errors after and before a fit; infinite if those after it are not finite."""
-    ratio = float(np.sqrt(np.mean(_growths(before, after) ** 2)))
+def error_growth(before: PredictionErrors, after: PredictionErrors, resolved: bool = False) -> float:
+    """Ratio of the RMS position errors after and before a fit; infinite if those after it are not finite.
+
+    If `resolved`, differences below the resolution are no growth.
+    """
+    ratio = float(np.sqrt(np.mean(_growths(before, after if resolved else after._replace(resolution=0.0)) ** 2)))
     return ratio if np.isfinite(ratio) else np.inf
 
 
 def predicts_worse(before: PredictionErrors, after: PredictionErrors) -> bool:
     """Whether a fit predicts worse than before, over all coordinates or one of them clearly."""
-    return not error_growth(before, after) <= WORST_GROWTH or bool(worse_coordinates(before, after).any())
+    return not error_growth(before, after, True) <= WORST_GROWTH or bool(worse_coordinates(before, after).any())
 
 
 def worse_coordinates(before: PredictionErrors, after: PredictionErrors) -> Bool[np.ndarray, "n"]:

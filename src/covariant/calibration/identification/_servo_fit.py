@@ -112,16 +112,15 @@ def fit_servos(
     for z in search.aside(point):
         minima.append(search.descend(z, progress, rounds, STEPS))
         point = search.better(point, minima[-1])
-    search = search.scaled(point)
+    search = search.scaled(point.blocks.rest[0])
     point = search.weighed(point)
     idle, demanded = search.idle(point), search.demanded(point.z)
     x = np.where(idle, np.maximum(ABOVE * demanded - families[0].first, 0.0), point.z * search.sizes)
     # Rounded, a number at its bound would be beyond it.
     x = np.maximum(x, search.least)
     blocks, outer = point.blocks, np.outer(search.sizes, search.sizes)
-    prior, information = np.eye(len(x)) / PRIOR**2, blocks.information
-    inverse = np.linalg.inv(information + prior)
-    covariance = outer * (block_covariance(blocks.z, information, inverse, prior) + search.between(point, minima))
+    covariance, inverse = _covariance(blocks)
+    covariance = outer * (covariance + search.between(point, minima))
     family = families[0]
     # Integration steps of a few milliseconds bias the numbers in every window alike, which blocks do not show.
     values = np.asarray(family.values(x))
@@ -131,7 +130,7 @@ def fit_servos(
     times = [of_times.get(number.number, 0.0) if number.group == "servo" else 0.0 for number in family.numbers]
     integration_error = np.where(np.array(times) > 0, times, RELATIVE_ACCURACY * np.abs(values))
     covariance += np.diag(integration_error**2)
-    known = Determined.of(family, x, search.sizes, information / outer, covariance)
+    known = Determined.of(family, x, search.sizes, blocks.information / outer, covariance)
     reached = search.scale, search.length / 2, x, blocks.loss
     beyond = tuple((family.names[i], float(demanded[i])) for i in np.flatnonzero(idle))
     alike = late_alike(family, x, outer * inverse)
@@ -156,8 +155,8 @@ def own_numbers(
     longest = max((float(record.t[-1] - record.t[0]) for record in records), default=0.0)
     length = WINDOW if longest > 1.5 * WINDOW else 3 * SETTLING
     search = _Search.of([family] * len(records), records, between, late, length)
-    search = search.scaled(Point.at(search, x))
     errors, slopes = search.blocks(x).rest
+    search = search.scaled(errors)
     ends = np.cumsum(search.counts)[:-1]
     usual = slope * search.sizes
     for k, own, its in zip(search.used, np.split(errors, ends), np.split(slopes, ends, 1), strict=True):
@@ -269,7 +268,7 @@ class _Search(NamedTuple):
     def better(self, point: Point, other: Point, margin: float = 0.0) -> Point:
         """The better of two points, or the better numbers of each part if these predict better together; the other
         point is better by a margin at least."""
-        search = self.scaled(point)
+        search = self.scaled(point.blocks.rest[0])
         _, own = self.joints
         loss, less = (search.by_part(each.blocks.rest[0]) for each in (point, other))
         takes = less < loss - margin
@@ -301,7 +300,7 @@ class _Search(NamedTuple):
         for group in (each[k : k + count] for each in candidates for k in range(0, len(each), count)):
             batch = (list(group) * count)[:count]
             residuals = self._residuals(batch, batch[0], [], np.zeros((count, len(self.rigid))))
-            search = search._replace(scale=search._scales(residuals[0])) if (search.scale == 1).all() else search
+            search = search.scaled(residuals[0]) if (search.scale == 1).all() else search
             tried += batch
             losses += [search.by_part(each) for each in residuals]
         if not np.isfinite(losses).any(axis=0).all():
@@ -321,8 +320,8 @@ class _Search(NamedTuple):
         none, candidates = np.zeros(len(first)), []
         demanded, servos = self.demanded(none), self.logs[0].drive(none).servos
         stiffness = dict(zip(servos.input_names, np.asarray(servos.stiffness), strict=False))
-        usual = float(np.mean(np.asarray(servos.stiffness)))
-        stiffness = np.array([stiffness.get(f"cmd_{n.target}", usual) for n in self.logs[0].family.numbers])
+        own = (stiffness.get(f"cmd_{each.target}") for each in self.logs[0].family.numbers)
+        stiffness = np.array([np.mean(servos.stiffness) if each is None else each for each in own])
         times, factors = (None, *FIRST_TIMES), STIFFNESS_FACTORS[: 3 if stiff.any() else 1]
         for delay in times if late.any() else (None,):
             x = none if delay is None else np.where(late, delay - first, 0.0)
@@ -349,7 +348,7 @@ class _Search(NamedTuple):
         # Its prior would pull a number that does not act to where it does.
         free = Fixed(np.diag(1.0 * self.idle(point)), z)
         for _ in range(most // STEPS):
-            search = self.scaled(point)
+            search = self.scaled(point.blocks.rest[0])
             point = search.weighed(point)
             before = point.blocks.loss.sum()  # without the prior, which is large for a limit that does not act
             point = minimise(search, point, free, lambda _: progress(next(rounds)), STEPS)
@@ -359,10 +358,8 @@ class _Search(NamedTuple):
 
     def aside(self, point: Point) -> list[np.ndarray]:
         """Unknowns on either side of a point, along the combination of those of each part that the logs tell least."""
-        blocks, own = self.scaled(point).weighed(point).blocks, self.joints[1]
-        prior, step = np.eye(len(own)) / PRIOR**2, np.zeros(len(own))
-        inverse = np.linalg.inv(blocks.information + prior)
-        covariance = block_covariance(blocks.z, blocks.information, inverse, prior)
+        covariance, own = _covariance(self.scaled(point.blocks.rest[0]).weighed(point).blocks)[0], self.joints[1]
+        step = np.zeros(len(own))
         for part in np.unique(own):
             its = np.flatnonzero((own == part) & ~self.one_sided)
             variances, axes = np.linalg.eigh(covariance[np.ix_(its, its)])
@@ -388,18 +385,16 @@ class _Search(NamedTuple):
         """Least steps (p,) that the bounds of the numbers permit."""
         return self.least / self.sizes - z
 
-    def scaled(self, point: Point) -> "_Search":
-        """The search with the scale of the errors at a point."""
-        return self._replace(scale=self._scales(point.blocks.rest[0]))
-
-    def _scales(self, errors: Float[np.ndarray, "B R n"]) -> Float[np.ndarray, "n"]:
-        """Robust standard deviations of the errors of each joint in the windows in which it moves, and no less than
-        rounding to ticks makes: a joint that is left standing has no errors, however wrong its numbers are."""
+    def scaled(self, errors: Float[np.ndarray, "B R n"]) -> "_Search":
+        """The search with the scale of these errors: their robust standard deviations in the windows in which a joint
+        moves, and no less than rounding to ticks makes. A joint that is left standing has no errors, however wrong its
+        numbers are."""
         measured, tick = self._measured, np.asarray(self.logs[0].family.file.quantum or 0.0)
         known = np.isfinite(measured)
         moves = np.max(np.where(known, measured, -np.inf), 1) - np.min(np.where(known, measured, np.inf), 1) > tick
         told = np.where(known & (moves | ~moves.any(axis=0))[:, None], errors, np.nan)
-        return np.maximum([scale_of(column) for column in np.moveaxis(told, -1, 0)], tick / np.sqrt(12))
+        scales = [scale_of(column) for column in np.moveaxis(told, -1, 0)]
+        return self._replace(scale=np.maximum(scales, tick / np.sqrt(12)))
 
     def weighed(self, point: Point) -> Point:
         """The point with its errors weighed by the scale."""
@@ -474,6 +469,13 @@ class _Search(NamedTuple):
         parts = min(max(math.ceil(BLOCKS_PER_NUMBER * p / windows), 1), rows)
         starts = np.linspace(0, rows, parts, endpoint=False).astype(int)
         return np.add.reduceat(scores, starts, axis=1).reshape(-1, p)
+
+
+def _covariance(blocks: Blocks) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, "p p"]]:
+    """Covariance of the unknowns with their prior, and what it would be for independent errors."""
+    prior = np.eye(len(blocks.zz)) / PRIOR**2
+    inverse = np.linalg.inv(blocks.information + prior)
+    return block_covariance(blocks.z, blocks.information, inverse, prior), inverse
 
 
 def _together(windows: Sequence[np.ndarray]) -> np.ndarray:

@@ -109,18 +109,20 @@ class _Folder(NamedTuple):
         counts = np.array([len(self.records[k].t) for k in places])
         only = "" if len(among) == len(self.jobs) else f" Only the {len(among)} logs between changes of a zero count."
         most = min(MOST_ROWS * (1 + JUDGE), counts.sum())
-        if most == counts.sum() and len(places) < FEWEST_LOGS:
+        if len(places) < 2 or (most == counts.sum() and len(places) < FEWEST_LOGS):
             return _Used(places, 0, only.strip())
-        telling = [places[k] for k in most_informative([self.records[k] for k in places], int(most))]
+        step, each = round(1 + 1 / JUDGE), [self.records[k] for k in places]
+        telling = most_informative(each, int(most))
+        if len(telling) < step:  # of long logs the next one judges
+            telling = most_informative(each, int(counts[telling].sum()) + 1)
         # Logs in which hardly anything moves would judge any fit to be good.
-        step = round(1 + 1 / JUDGE)
-        judging = telling[step - 1 :: step] or telling[1:]
-        chosen = [k for k in telling if k not in judging]
+        judging = [places[k] for k in telling[step - 1 :: step] or telling[-1:]]
+        chosen = [places[k] for k in telling if places[k] not in judging]
         lost = f"; {len(self.failed)} could not be used, the first: {self.failed[0]}" if self.failed else ""
         read = f"{len(places)} read of " * (len(places) < len(among))
         sentence = (
             f"Of {read}{len(among)} logs the {len(telling)} that tell most by the determinant of their information are "
-            f"used: {len(chosen)} are fitted, and {len(judging)}, each fourth in that order, judge{lost}."
+            f"used: {len(chosen)} are fitted, and {len(judging)} judge{lost}."
         )
         return _Used([*chosen, *judging], len(judging), f"{sentence}{only}")
 

@@ -193,8 +193,7 @@ def servo_lines(draft: Draft, joints: Joints) -> list[str]:
         lines += ["", f"[servo.{_key(name)}]"]
         lines += [f"like = {quoted(first)}  # servos of one type; without this line each has its own"] * bool(first)
         # Damping and dry friction are those of a gear under its own load, and others in each joint.
-        own = {key: values[key] for key in ("damping", "coulomb")} if first else values
-        for key, (value, what) in own.items():
+        for key, (value, what) in ({k: values[k] for k in ("damping", "coulomb")} if first else values).items():
             rounded = float(f"{value:.3g}")
             lines.append(f"{key} = {rounded!r}  {marked([rounded])}; {what}")
         if not first:
